@@ -13,7 +13,7 @@ from small_survey import E0, LEVEL, N0, TOML, camera_lines, rows_of, small_surve
 from geo.crs import parse_crs
 from survey.control.reading import merge_control, read_control
 from survey.errors import ControlError
-from survey.folder.control import checkpoint_warnings, find_control, mark_residuals
+from survey.folder.control import checkpoint_findings, find_control, mark_residuals
 from survey.folder.found import find_survey, survey_inputs
 from survey.folder.sfm_views import require_solvable
 from survey.folder.survey import load_survey
@@ -180,9 +180,13 @@ def test_check_points_that_no_photograph_shows_are_named(tmp_path, height):
     lines = [f"{name},{E0 + east},{N0},{height}" for name, east in (("near", 0.0), ("far", 60.0))]
     rods = "\n".join(["name,easting,northing,height", *lines])
     survey = load_survey(with_control(tmp_path, 'checkpoints = "rods.csv"', rods__csv=rods))
-    assert said(survey, "no photograph shows") == [
-        "1 check point that no photograph shows, so that nothing is compared with it: far"
-    ]
+    message = "1 check point that no photograph shows, so that nothing is compared with it: far"
+    # That lowers no verdict on the other; where none is shown, their place is doubted.
+    assert (message in survey.findings.assumptions, said(survey, "no photograph shows")) == (True, [])
+    (folder := tmp_path / "far").mkdir()
+    alone = "\n".join(["name,easting,northing,height", lines[1]])
+    survey = load_survey(with_control(folder, 'checkpoints = "rods.csv"', rods__csv=alone))
+    assert said(survey, "no photograph shows") == [message]
 
 
 def test_check_points_are_looked_for_through_the_water_that_is_there(tmp_path):
@@ -193,9 +197,9 @@ def test_check_points_are_looked_for_through_the_water_that_is_there(tmp_path):
     low = replace(survey.water, point=(*survey.water.point[:2], survey.water.point[2] - 4.0))
     corners = np.array([[-30.0, -30.0], [-30.0, 30.0], [30.0, -30.0], [30.0, 30.0]])
     higher = Departure(np.column_stack([corners, np.full(4, 4.0)]), np.full(4, 0.01))
-    assert not checkpoint_warnings(points, first, low, None)
+    assert not checkpoint_findings(points, first, low, None).warnings
     for water, departure in ((survey.water, None), (low, higher)):
-        (warning,) = checkpoint_warnings(points, first, water, departure)
+        (warning,) = checkpoint_findings(points, first, water, departure).warnings
         assert "no photograph shows" in warning
 
 

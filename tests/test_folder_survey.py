@@ -306,7 +306,7 @@ def test_local_poses_need_an_origin_and_take_their_frame_from_it(tmp_path):
     centres = [view.camera.centre for view in survey.views]
     assert centres == pytest.approx(np.array([[3.0 * i, 0.0, 20.0] for i in range(4)]), abs=1e-12)
     assert survey.views[0].lens.model == "SIMPLE_RADIAL"
-    lens, bent = survey.findings.warnings
+    (lens,), bent = survey.findings.warnings, survey.findings.assumptions[-1]
     assert lens.startswith(
         "[cameras] model = PINHOLE and [cameras] focal_px = 100.0 in survey.toml has no effect: spar"
     )

@@ -245,7 +245,7 @@ def test_a_size_of_the_settings_that_a_model_contradicts_is_said_not_to_be_used(
     (folder / "sparse" / "images.txt").write_text("".join(lines))
     with (folder / "survey.toml").open("a") as file:
         file.write(f"[local]\norigin = [{E0}, {N0}, {LEVEL}]\n")
-    warning, _of_straight_rays = load_survey(folder).findings.warnings
+    (warning,) = load_survey(folder).findings.warnings
     assert warning.startswith("[cameras] size_px = [640, 480] in survey.toml has no effect: sparse has a lens")
 
 

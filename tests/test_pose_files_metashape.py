@@ -198,8 +198,9 @@ def test_without_accuracies_or_with_an_antenna_the_reference_is_not_used(tmp_pat
 
 def test_water_makes_straight_rays_bent_and_check_says_so(tmp_path, block):
     survey = loaded(tmp_path, block, cameras_xml(block), more="[water]\nlevel_m = 2106.0\nrefractive_index = 1.333")
-    (warning,) = [text for text in survey.findings.warnings if "refraction" in text]
-    assert warning.startswith("Metashape ignores refraction")
+    (said,) = [text for text in survey.findings.assumptions if "refraction" in text]
+    assert said.startswith("Metashape ignores refraction")
+    assert pose_choice(survey, "fixed", free_water=False)[1] == "set by --poses, though Metashape ignored refraction"
     assert pose_choice(survey, "auto", free_water=False)[0] == "refine"
 
 

@@ -226,7 +226,10 @@ def test_method_and_limitations_come_before_the_pictures(plane_report):
 def test_no_picture_is_wider_than_the_page(plane_report):
     page = plane_report.run.report_html_path.read_text(encoding="utf-8")
     rules = re.findall(r"[^{}]*img\s*{([^}]*)}", page.partition("</style>")[0])
-    assert rules == [" width: 100%; height: auto; display: block; "]
+    assert rules == [
+        " width: 100%; height: auto; display: block; ",
+        " max-height: 76mm; width: auto; max-width: 100%; ",
+    ]
 
 
 def test_every_number_in_report_html_stays_with_its_unit(plane_report):

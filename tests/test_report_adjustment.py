@@ -113,10 +113,12 @@ def test_correlations_leave_out_what_was_not_to_move(facts):
 
 def test_the_page_has_verdicts_control_and_the_uncertainty_of_all_heights(facts):
     figures = figures_of(facts)
-    page = render_page(figures, [])
+    level, *others = figures["adjustment"]["parameters"]
+    lost = replace(level, status=Status.UNKNOWN, verdict="not observable: 1 sigma is +- 2 m")
+    page = render_page(figures | {"adjustment": figures["adjustment"] | {"parameters": (lost, *others)}}, [])
     assert "<h2>Adjustment</h2>" in page
-    for row in facts.adjustment.parameters:
-        assert typeset(f"{row.name} {row.verdict}") in page
+    # In words what has no value; of the others the table has the values.
+    assert [typeset(f"{row.name} {row.verdict}") in page for row in (lost, *others)] == [True, *[False] * len(others)]
     assert "gcp2" in page
     assert "tandard deviation by water, lens and poses: " in page
 

@@ -15,7 +15,7 @@ from survey.report.page import render_page
 from survey.report.photographs import PhotographFigures, flight_time, table, taken_of, taken_rows
 from survey.settings.config import ReportConfig, parse_config
 
-GOOD = PhotographFigures("b.jpg", 0.01, 0.05)
+GOOD = PhotographFigures("b.jpg", 0.01, 0.06)
 
 
 def test_every_photograph_is_listed_with_its_use():
@@ -26,7 +26,10 @@ def test_every_photograph_is_listed_with_its_use():
     )
     folded = table(photographs, ["c.jpg"])[-1]
     assert isinstance(folded, Folded)
-    assert folded.summary == "All 4 photographs, 1 of them left out"
+    assert (
+        folded.summary
+        == "All 4 photographs, 1 of them left out; listed are those with more than 5.0\N{NO-BREAK SPACE}% left out"
+    )
     assert folded.is_open
     assert [row[:2] for row in folded.table.rows] == [
         ("a.jpg", "little of it: more than half white"),

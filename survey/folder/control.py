@@ -253,12 +253,12 @@ def mark_warnings(control: Control, views: Sequence[View], water: FlatWater | No
     return named(names, "mark", "far from where the pose shows its point, to be checked")
 
 
-def checkpoint_warnings(
+def checkpoint_findings(
     checkpoints: Sequence[Checkpoint], views: Sequence[View], water: FlatWater | None, departure: Departure | None
-) -> list[str]:
-    """Warnings about check points that no photograph shows by its pose, and where heights of all may be depths."""
+) -> Findings:
+    """What check points no photograph shows by its pose, a warning if none is shown or heights of all may be depths."""
     if not checkpoints:
-        return []
+        return Findings()
     places = np.array([point.local for point in checkpoints])
     above = np.full(len(places), np.inf) if water is None else height_above(water, departure, places)
     wet, seen = above < 0.0, np.zeros(len(places), bool)
@@ -267,18 +267,21 @@ def checkpoint_warnings(
             if part.any():
                 seen[part] |= view.camera.sees(view.camera.project(places[part], over))
     unseen = [point.name for point, is_seen in zip(checkpoints, seen, strict=True) if not is_seen]
-    warnings = named(unseen, "check point", "that no photograph shows, so that nothing is compared with it")
+    said = tuple(named(unseen, "check point", "that no photograph shows, so that nothing is compared with it"))
+    # A line of photons passes over more than the flight; that lowers no verdict on the rest.
+    findings = Findings(warnings=said) if len(unseen) == len(places) else Findings(assumptions=said)
     if water is None:
-        return warnings
+        return findings
     flying = float(np.median(height_above(water, departure, np.array([view.camera.centre for view in views]))))
     if (above > 0.0).all() or (above < -_DEEP * flying).all():
         side = "over" if above[0] > 0.0 else "under"
         low, high = np.sort(np.abs(above))[[0, -1]]
-        warnings.append(
+        message = (
             f"all {len(above)} check points lie {side} the water, by {length(low)} to {length(high)}: if their heights "
             "are depths, call the column depth; if they are not, check the level of the water and its sign"
         )
-    return warnings
+        findings += Findings(warnings=(message,))
+    return findings
 
 
 def read_ground(

@@ -255,11 +255,12 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
         len(find_poses(found.folder)) > 1,
     )  # fmt: skip
     warnings = [*angle_warnings(poses, file.frame), *unused_keys(circumstances)]
+    bent: tuple[str, ...] = ()
     frame, views = local_frame.views_in_local(found, file, poses)
     if file.tool is not None and found.config.water is not None:
-        warnings.append(
-            f"{file.tool} ignores refraction: tie points under water have biased its poses; the plan says whether they "
-            "are refined, and with [cameras] position_std_m they are in any case"
+        bent = (
+            f"{file.tool} ignores refraction: tie points under water have biased its poses, which are therefore "
+            "adjusted with bent rays unless --poses fixed keeps them",
         )
     centres = np.array([view.camera.centre for view in views])
     warnings += require_near(found.control.points, frame.crs_from_local(centres), frame.crs)
@@ -275,7 +276,7 @@ def read_file_poses(found: Found, path: Path) -> tuple[PlacedViews, Path | None,
     else:
         priors = {name: replace(prior, attitude=None) for name, prior in priors_of_gps(found, frame, views).items()}
     placed_views = PlacedViews(found, frame, views, Observations(points, priors=priors), Provenance(file.tool, misses))
-    return placed_views, file.masks, findings + of_place + of_datum + of_clicks + Findings(warnings=tuple(warnings))
+    return placed_views, file.masks, findings + of_place + of_datum + of_clicks + Findings(bent, tuple(warnings))
 
 
 def _datum(found: Found, file: PoseFile) -> tuple[DatumStd, Findings]:

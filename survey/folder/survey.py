@@ -13,7 +13,7 @@ from geo.transformation import lon_lat
 from refract import FlatWater
 from survey.errors import FILE_NAME, Findings, SurveyError
 from survey.folder.checked_control import checked_parts
-from survey.folder.control import checkpoint_warnings, mark_warnings, place_control, read_ground
+from survey.folder.control import checkpoint_findings, mark_warnings, place_control, read_ground
 from survey.folder.found import Found, find_survey
 from survey.folder.headers import far_from_others
 from survey.folder.heights import exif_height_warnings, low_flight_warnings, place_of, start_height_warnings
@@ -117,7 +117,7 @@ def load_survey(
     ground, added = read_ground(
         found.folder, water.config, placed.frame, _seen(placed), water.above, is_level_known=water.is_level_known
     )
-    findings += added + Findings(warnings=tuple(_warnings(placed, water)))
+    findings += added + _doubts(placed, water)
     config = water.config
     if found.poses_path is not None and found.poses_path.is_relative_to(found.folder):
         poses_name = found.poses_path.relative_to(found.folder).as_posix()
@@ -250,8 +250,8 @@ def _seen(placed: PlacedViews) -> np.ndarray:
     return centres if points is None else np.concatenate([centres, points])
 
 
-def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
-    """Warnings about probable mistakes; raises where the survey cannot be as it is given.
+def _doubts(placed: PlacedViews, water: _LocalWater) -> Findings:
+    """What is said about probable mistakes; raises where the survey cannot be as it is given.
 
     A focal length comes first, as others follow from it. What does not need poses was held against the GPS positions
     before structure from motion already.
@@ -271,7 +271,7 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
             "exposures may remain"
         )
     if not is_posed:
-        return warnings
+        return Findings(warnings=tuple(warnings))
     in_crs = frame.crs_from_local(centres)
     heights = in_crs[:, 2] * height_unit_m(crs)
     warnings += far_from_others(np.array(list(headers)), centres[:, :2], heights, "pose")
@@ -284,4 +284,5 @@ def _warnings(placed: PlacedViews, water: _LocalWater) -> list[str]:
         over_water = dict(zip(headers, above.tolist(), strict=True))
         warnings += start_height_warnings(over_water, headers, level_m, at, crs)
         warnings += exif_height_warnings(dict(zip(headers, heights.tolist(), strict=True)), headers)
-    return warnings + checkpoint_warnings(seen.checkpoints, views, water.plane, water.departure)
+    findings = checkpoint_findings(seen.checkpoints, views, water.plane, water.departure)
+    return Findings(warnings=tuple(warnings)) + findings

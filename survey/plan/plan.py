@@ -259,8 +259,10 @@ def pose_choice(survey: Survey, asked: str, *, free_water: bool) -> tuple[str, s
             "or leave out --poses fixed"
         )
     require_placeable(survey.config.control.reference, asked)
+    tool = survey.provenance.tool
     if asked != Poses.auto:
-        return asked, "set by --poses"
+        is_straight = asked == Poses.fixed and tool is not None and survey.water is not None
+        return asked, "set by --poses" + (f", though {tool} ignored refraction" if is_straight else "")
     reason = _reason_to_refine(survey, free_water=free_water)
     return _choice_by_check(survey) if reason is None else ("refine", reason)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from survey.adjust.block.on_ground import NAMES, GroundFit
 from survey.adjust.block.state import NUM_RELIEF
-from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter
+from survey.adjust.result.adjustment import Adjustment, ControlResidual, Parameter, Status
 from survey.adjust.result.parts import Part, common_error, parts_of_adjustment
 from survey.display.blocks import Block, Rows, Sentences, Table, Text
 from survey.display.quantities import NO_BREAK, LengthUnit, count, decimals_of, length, number
@@ -146,7 +146,9 @@ def adjustment(found: dict[str, Any] | None) -> list[Block]:
         )
         blocks.append(Text(note))
     if parameters := found["parameters"]:
-        blocks += [parameter_table(parameters), Sentences([f"{row.name} {row.verdict}" for row in parameters])]
+        # The table has what the sentences of the others say.
+        unknown = [f"{row.name} {row.verdict}" for row in parameters if row.status == Status.UNKNOWN]
+        blocks += [parameter_table(parameters), *([Sentences(unknown)] if unknown else [])]
     observations = Table(
         ("observations", "number", "1 sigma [px]", "variance factor (correlated errors)"),
         [

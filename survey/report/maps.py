@@ -144,7 +144,7 @@ def draw_view(path: Path, facts: ReportFacts, height_maps: Sequence[HeightMap]) 
     label = f"height over the local origin [{LengthUnit.of_heights().name}]"
     _bar(right, scale, label, is_depth=depth is not None)
     canvas.save(figure, path)
-    words = f"Another view confirms {share_confirmed:.0%} of the pixels; the others are left grey."
+    words = f"Another view confirms {share(share_confirmed)} of the pixels; the others are left grey."
     return canvas.Picture(path, "A photograph and its depth map", words)
 
 
@@ -173,15 +173,13 @@ def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> 
     unit, (low, high) = LengthUnit.of([rms]), (limit(place, axis=0) for limit in (np.min, np.max))
     _, axes = canvas.map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
     # An arrow of two standard deviations spans the distance to the next.
-    scale, shown = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place)), 10.0 ** np.floor(np.log10(2.0 * rms))
-    rows = ((before, "before", 0.66, OBLIQUE, 0.002), (after, "after", 0.93, INK, 0.003))
-    for shift, when, key_x, colour, width in rows:
-        arrows = axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
-        text = f"{unit.number(shown)} {unit.name} {when}"
-        axes.quiverkey(arrows, key_x, 1.075, shown, text, labelpos="E", labelcolor=SOFT, fontproperties={"size": 8.5})
+    scale = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place))
+    for shift, colour, width in ((before, OBLIQUE, 0.002), (after, INK, 0.003)):
+        axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
     words = (
         "Displacements of cells of the bed against the other photographs, less what heights explain: light as over "
-        "still water, dark with the surface that was found."
+        "still water, dark with the surface that was found. An arrow an eighth as long as the map is wide means "
+        f"{unit.text(scale * (high - low)[0] / 8.0)}."
     )
     subtitle = (
         f"{figure_text(surfaces.shown)}, {unit.number(rms)} {unit.name} before and {unit.number(left)} {unit.name} "

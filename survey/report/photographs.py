@@ -22,8 +22,8 @@ _LEAST_OF_MEDIAN, _FEWEST_POINTS = 0.25, 100
 _BLURRED = 0.3
 # Tables of more photographs open on a click.
 _FEW = 40
-# A share is said that is not 0.0 %; the use of a photograph of which nothing is left out.
-_LEAST_SAID, _WHOLE = 0.0005, "yes"
+# A share is said that is not 0.0 %; a photograph is listed of which more than _LISTED is left out, or all.
+_LEAST_SAID, _LISTED, _WHOLE = 0.0005, 0.05, "yes"
 # Cameras with this many serial numbers or fewer are listed by them.
 _FEW_SERIALS = 4
 
@@ -93,14 +93,15 @@ def table(photographs: tuple[PhotographFigures, ...], left_out: Sequence[str] = 
     rows = [
         (each.name, _use(each), share(each.saturated), share(each.outlying))
         for each in photographs
-        if _use(each) != _WHOLE or max(each.saturated, each.outlying or 0.0) >= _LEAST_SAID
+        if _use(each) != _WHOLE or max(each.saturated, each.outlying or 0.0) > _LISTED
     ]
     rows += [(name, "left out: no pose", "", "") for name in left_out]
     titles = ("photograph", "used", "white, of its pixels", "differing from all others, of the points in it")
     means: list[Block] = [Rows(shares)] if (shares := left_out_shares(photographs)) else []
     message = f"All {num} photographs, {len(left_out)} of them left out"
     if not rows:
-        return [*means, Text(f"{message}; each is used whole.")]
+        return [*means, Text(f"{message}; at most {share(_LISTED)} of each.")]
+    message += f"; listed are those with more than {share(_LISTED)} left out"
     return [*means, Folded(message, Table(titles, sorted(rows), num_texts=2), len(rows) <= _FEW)]
 
 

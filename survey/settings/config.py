@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -374,7 +375,9 @@ def dump_config(config: SurveyConfig) -> str:
 
 def settings_text(table: dict) -> str:
     """A table as TOML, without what is not set."""
-    return tomli_w.dumps(_without_none(table))
+    text = tomli_w.dumps(_without_none(table))
+    # Lists of numbers on one line, as people write them.
+    return re.sub(r"\[\n([-+.,\w\s]+?),\n\]", lambda found: f"[{' '.join(found[1].split())}]", text)
 
 
 def _without_none(table: dict) -> dict:

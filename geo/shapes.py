@@ -90,7 +90,7 @@ def ground_of(cloud: Cloud, path: object) -> tuple[Cloud, tuple[str, ...]]:
     out, kinds = excluded_points(cloud)
     if out.all():
         raise UnreadableFile(f"no point of {path} is of the ground: it holds {kinds}; give the points of the bed.")
-    return masked_cloud(cloud, ~out), (f"{path}: {kinds} are left out",) if kinds else ()
+    return masked_cloud(cloud, ~out), (f"{path}: of its points {kinds} are left out",) if kinds else ()
 
 
 def masked_cloud(cloud: Cloud, keep: np.ndarray) -> Cloud:

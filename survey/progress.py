@@ -218,6 +218,7 @@ class Progress:
         self._last_line = now
         share = f"{task.percentage:.0f} %{' of the run' if self._expected else ''}" if task.total else ""
         left = f"about {rough(task.time_remaining)} left" if task.time_remaining else f"{clock(step.seconds)} so far"
+        left = "" if task.finished else left
         text = f"{step.title}: {', '.join(part for part in (share, left, detail) if part)}"
         if self._cell is None:
             self._emit(text)

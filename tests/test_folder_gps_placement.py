@@ -164,7 +164,7 @@ def test_poses_with_axes_and_a_scale_of_their_own_are_placed_by_gps_and_it_is_sa
     free = random_similarity(np.random.default_rng(seed))
     survey = Draw(tmp_path / "s").load(write, changed(draw_block(), free))
     assert most_missed_px(survey, draw_block()) < CLOSE_PX
-    (said,) = [text for text in survey.findings.warnings if "are their own" in text]
+    (said,) = [text for text in survey.findings.assumptions if "are their own" in text]
     assert f"a scale of {1.0 / free.scale:.4g} and a rotation by" in said
     assert {prior.source for prior in survey.observations.priors.values()} == {"GPS EXIF"}
     if write in (colmap_text, colmap_binary):

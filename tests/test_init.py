@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import Terminal, bathynerf, fake_module
+import typer
+from command_line import Terminal, bathynerf, fake_module, raising
 from foreign_block import HEIGHT, SIZE, draw_block, in_utm, write_images
 from small_survey import unposed, write_image
 from test_folder_gps_placement import colmap_text
@@ -134,6 +135,10 @@ def test_a_mistyped_answer_is_asked_for_again(monkeypatch):
     said = " ".join(terminal.getvalue().split())
     assert 'the answer is "deep", expected a number such as 12.34, 12.34 sea, or dry' in said
     assert "the height of the water in metres is not known" in said
+    # Ctrl-C and Ctrl-D at a question end the command as anywhere else.
+    monkeypatch.setattr("typer.prompt", raising(typer.Abort()))
+    with pytest.raises(KeyboardInterrupt):
+        asking(InitOptions(), needs_level=True).with_level("in metres", can_do_without=False)
     for level in ("nan", "1e9"):
         assert (
             f'the answer is "{level}", expected a number such as 12.34, 12.34 sea, or dry; levels are -500 to 9000 m'

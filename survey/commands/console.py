@@ -146,6 +146,9 @@ def asking(told: InitOptions, *, needs_level: bool) -> InitOptions:
         while True:
             try:
                 return read(typer.prompt("\n".join(lines), default="", show_default=False, err=True).strip())
+            except typer.Abort as error:
+                # Ctrl-C or Ctrl-D at the question.
+                raise KeyboardInterrupt from error
             except ValueError as error:
                 say_error(str(error))
 

@@ -249,10 +249,8 @@ def _placed(
         f"{fit.std_m[2]:.2g} m up"
     )
     if similarity is fit.similarity:
-        warning = f"the axes and scale of the poses in {name} are their own: placed with {fit.describe()} {placed_by}"
-        findings = Findings(warnings=(warning,))
+        note = f"the axes and scale of the poses in {name} are their own: placed with {fit.describe()} {placed_by}"
     else:
         note = f"{name} does not state its place; its axes and scale are kept, and it is placed {placed_by}"
-        findings = Findings((note,))
     file = replace(file, frame=PoseFrame.ENU, crs=None, tool=file.tool or "the program of the poses")
-    return PlacedPoses(file, placed, (similarity, gps.frame)), findings
+    return PlacedPoses(file, placed, (similarity, gps.frame)), Findings((note,))

@@ -199,7 +199,11 @@ def _vertical(
         names, plan = {info.name for info in query_crs_info("EPSG", PJType.COMPOUND_CRS)}, CRS(horizontal).name
         chosen = next((system for system in systems if f"{plan} + {system.name}" in names), None)
     if chosen is None and systems and options.ask is not None:
-        lines = ["Heights of the water and of control:", *listed, "Code, or empty for mean sea level (EGM96)"]
+        lines = [
+            "In which heights are the water and control known?",
+            *listed,
+            "Code, or empty for mean sea level (EGM96)",
+        ]
         by_code = {"": None, **{str(system.to_epsg()): system for system in systems}}
 
         def read(choice: str) -> CRS | None:

@@ -88,10 +88,11 @@ class Page:
             held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": modifiers}
             self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
 
-    def click(self, x: float, y: float) -> None:
-        """Press and release the left button at a place [px]."""
+    def click(self, x: float, y: float, modifiers: int = 0) -> None:
+        """Press and release the left button at a place [px]; the modifier 8 is Shift."""
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            held = {"button": "left", "clickCount": 1, "modifiers": modifiers}
+            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
 
     def press(self, key: str) -> None:
         """Press and release a key."""

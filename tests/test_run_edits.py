@@ -10,6 +10,7 @@ from stored_run import plane_stored, run_of
 
 import bathynerf as public
 from geo.las import read_cloud
+from survey.display.quantities import count
 from survey.errors import SurveyError
 from survey.export.export import cloud_of
 from survey.folder.survey import load_survey
@@ -68,7 +69,7 @@ def test_a_deleted_point_gets_no_class_and_a_step_that_changes_nothing_is_none(r
     edits.classify(np.array([3]), 41)
     edits.undo()
     assert edits.classes[3] == edits.classes[0]
-    assert str(edits) == f"2 deleted of {len(edits.classes):,} points"
+    assert str(edits) == f"2 deleted of {count(len(edits.classes))} points"
 
 
 def test_an_exported_cloud_has_the_edits_and_keeps_all_dimensions(run, stored, tmp_path):

@@ -91,6 +91,19 @@ def test_points_in_a_box_are_deleted_in_the_browser(tmp_path):
         assert not (Edits(run).classes == DELETED).any()
 
 
+def test_volumes_in_a_polygon_are_measured_in_the_browser(tmp_path):
+    shown = _load(small_run(tmp_path), ViewOptions())
+    with served(shown) as session, chromium.page_at(address(session.server, "localhost"), *SIZE) as page:
+        wait_until_drawn(page)
+        page.click_text("edit")
+        for number, (x, y) in enumerate(((0.5, 0.45), (0.6, 0.45), (0.6, 0.55)), 1):
+            page.click(x * SIZE[0], y * SIZE[1], modifiers=8)
+            page.until(f"document.body.innerText.includes('{number} corners')")
+        page.click_text("measure volumes in the polygon")
+        page.until("document.body.innerText.includes('water over the bed')")
+        assert page.value("document.body.innerText.includes('save volumes (GeoJSON)')")
+
+
 def test_a_page_opens_without_a_server(shown, tmp_path):
     write_page(tmp_path / "view.html", shown)
     with chromium.page_at((tmp_path / "view.html").as_uri(), *SIZE) as page:

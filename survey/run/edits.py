@@ -14,6 +14,7 @@ from geo.features import points_inside
 from geo.files import reporting_disk_errors
 from geo.las import CLASS_BATHYMETRIC, CLASS_GROUND, CLASS_NOISE, CLASS_WATER_SURFACE, classes_of
 from geo.shapes import NOT_GROUND
+from survey.display.quantities import count
 from survey.errors import SurveyError
 from survey.run.folder import RunDir
 from survey.run.stored import BED_FILE, StoredArrays, load_arrays, load_bed_columns, save_arrays
@@ -101,11 +102,11 @@ class Edits:
         changed = self.classes != self._computed
         counts = {DELETED: "deleted"} | {code: f"made class {code} ({name})" for code, name in CLASSES.items()}
         parts = [
-            f"{number:,} {words}"
+            f"{count(number)} {words}"
             for code, words in counts.items()
             if (number := int(np.count_nonzero(changed & (self.classes == code))))
         ]
-        return f"{', '.join(parts) or 'none'} of {len(changed):,} points"
+        return f"{', '.join(parts) or 'none'} of {count(len(changed))} points"
 
     def _add(self, rows: np.ndarray, kind: int) -> None:
         rows = np.asarray(rows)

@@ -21,6 +21,7 @@ SMALLEST = {
     "bench_conditions": "nothing -o {work} --seeds 1-1 --quality draft",
     "bench_error_time": "{work} --models vm --seconds 0.2",
     "bench_field": "{work} --objects ship --models vm --steps 5 --scale 0.05 --cells 16 --rays 64 --samples 8",
+    "bench_infrared": "-o {work} --seeds 1 --views 6",
     "bench_mesh": "{run} {survey} --methods delaunay",
     "bench_methods": "{survey} --methods sweep --qualities draft -o {work}",
     "bench_nerfstudio": "{work} --objects ship --models vm --seconds 0.1 --scale 0.05 --cells 16 --rays 64 --samples 8",

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import laspy
 import numpy as np
@@ -212,6 +213,11 @@ def test_two_runs_of_one_flight_are_said_to_be(tmp_path, began, is_said):
         [True] if is_said else []
     )
     assert shared_photographs(tmp_path / "a", tmp_path / "cloud.las") == []
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "report.json").write_text(json.dumps({"photographs": [{"name": "1.jpg"}]}))
+    shutil.copytree(tmp_path / "c", tmp_path / "d")
+    (said,) = shared_photographs(tmp_path / "c", tmp_path / "d")
+    assert said.startswith("both runs have 1 photographs of the same names, without a time: if they are of one flight")
 
 
 def test_volumes_after_an_alignment_on_stable_ground_hold_the_truth():

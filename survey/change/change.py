@@ -209,7 +209,7 @@ def volume_text(volume: Volume) -> str:
     """A volume with its interval of 95 %, to two digits of that, and its area."""
     half = 0.5 * (volume.interval95_m3[1] - volume.interval95_m3[0])
     digits = max(1 - math.floor(math.log10(half)), 0) if half > 0.0 else 0
-    text = f"{volume.volume_m3:+.{digits}f}".replace("-", MINUS)
+    text = f"{volume.volume_m3:+z.{digits}f}".replace("-", MINUS)
     return f"{text} m³ ± {half:.{digits}f} m³ (95 %) over {volume.area_m2:.4g} m²"
 
 

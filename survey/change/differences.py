@@ -205,18 +205,23 @@ def differences_of(
 
 
 def shared_photographs(first: Path, second: Path) -> list[str]:
-    """A note where two runs are of the same flight: they share its photographs by name, and its first moment."""
+    """A note where two runs are of the same flight: they share its photographs by name, and its first moment.
+
+    Where neither knows the moment and all names are the same, they probably are.
+    """
     if not (first.is_dir() and second.is_dir()):
         return []
     flights = [read_json_object(RunDir(path).report_json_path) for path in (first, second)]
     began = [(flight.get("taken") or {}).get("first") for flight in flights]
     names = [{each["name"] for each in flight.get("photographs", ())} for flight in flights]
     shared = names[0] & names[1]
-    if began[0] is None or began[0] != began[1] or not shared:
+    if began[0] != began[1] or not shared or (began[0] is None and names[0] != names[1]):
         return []
+    what = f"both runs are of the flight of {began[0]} and share {len(shared)} photographs"
+    if began[0] is None:
+        what = f"both runs have {len(shared)} photographs of the same names, without a time: if they are of one flight"
     return [
-        f"both runs are of the flight of {began[0]} and share {len(shared)} photographs: what differs is how they were "
-        "processed, and their errors are not independent (--common-correlation)"
+        f"{what}, what differs is how they were processed, and their errors are not independent (--common-correlation)"
     ]
 
 

@@ -222,7 +222,7 @@ function addControl(event) {
 
 const length = (values) => Math.hypot(...values);
 const axes = () => [...(state.is_geographic ? ["longitude", "latitude"] : ["easting", "northing"]), "height"];
-const metres = (values) => values.map((value) => value.toFixed(3)).join("  ");
+const metres = (values) => values.map((value) => value.toFixed(3).replace("-", "\u2212")).join("  ");
 
 function rms(point) {
   const found = Object.values(point.residuals).map(length);

@@ -110,7 +110,8 @@ def test_images_without_a_time_are_refused(tmp_path):
     ("rows", "message"),
     [
         (["2024-06-01T10:00:00,1.0", "2024-06-01T11:00:00,1.0"], "no time zone"),
-        (["2024-06-01T11:00:00Z,1", "2024-06-01T10:00:00Z,1", "2024-06-01T12:00:00Z,1"], "sort them"),
+        (["2024-06-01T11:00:00Z,1", "2024-06-01T10:00:00Z,1", "2024-06-01T12:00:00Z,1"], "line 3: .*sort the lines"),
+        (["2024-06-01T10:00:00Z,1", "2024-06-01T10:00:00Z,2", "2024-06-01T11:00:00Z,1"], "line 3: .*keep one"),
         (["ten,1.0", "eleven,1.0"], "is not a time"),
         (["2024-06-01T10:00:00Z,high", "2024-06-01T11:00:00Z,1.0"], "finite number"),
         (["2024-06-01T10:00:00Z"], "1 values were found, expected 2"),
@@ -120,6 +121,11 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
     write_gauge(tmp_path, *rows)
     with pytest.raises(ConfigError, match=message):
         read_series(tmp_path / "gauge.csv")
+
+
+def test_a_reading_that_overlapping_downloads_repeat_counts_once(tmp_path):
+    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T11:00:00Z,1.1", "2024-06-01T13:00:00+02:00,1.10")
+    assert [reading.level_m for reading in read_series(tmp_path / "gauge.csv").readings] == [1.0, 1.1]
 
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):

@@ -9,7 +9,7 @@ What is at fault raises ConfigError.
 import re
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
 from geo.crs import unit_named
@@ -110,8 +110,17 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
         readings.append(Reading(where, moment, level_m, std_m, texts[name], is_marker))
     if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
         readings.reverse()
-    if len(readings) < 2 or any(later.time <= earlier.time for earlier, later in pairwise(readings)):
-        raise ConfigError(f"{path} has {len(readings)} readings, expected two or more with rising times; sort them")
+    # Downloads that overlap repeat readings.
+    readings = [next(same) for _, same in groupby(readings, key=lambda reading: (reading.time, reading.level_m))]
+    if len(readings) < 2:
+        raise ConfigError(f"{path} has {len(readings)} readings, expected two or more at times around the flight")
+    for earlier, later in pairwise(readings):
+        if later.time <= earlier.time:
+            mend = "keep one of them" if later.time == earlier.time else "sort the lines by time"
+            raise ConfigError(
+                f"{later.where}: {later.time:%Y-%m-%d %H:%M:%S} UTC is not later than the reading before it "
+                f"({earlier.line}), expected rising times; {mend}"
+            )
     warnings = named(empty, "reading", f"of {path.name} without a level, left out")
     if "predicted" in names:
         warnings.append(

@@ -203,3 +203,13 @@ def test_sixteen_bits_have_the_detail_of_eight(tmp_path, rng):
     assert 16 / 256 <= sixteen.white == eight.white < 0.1
     # Grey of 8 bits is rounded.
     np.testing.assert_allclose(sixteen.detail, eight.detail, rtol=0.02)
+
+
+def test_twelve_bits_in_files_of_sixteen_are_not_called_black(tmp_path):
+    paths = {name: tmp_path / name for name in ("a.png", "b.png")}
+    for seed, path in enumerate(paths.values()):
+        cv2.imwrite(str(path), textured(seed).astype(np.uint16) * 16)
+    found = SimpleNamespace(images=paths, headers={name: SimpleNamespace(size_px=(400, 300)) for name in paths})
+    said = sharpness_text(found)
+    assert said.startswith("poor: photographs of 16 bits hold numbers of 12 bits")
+    assert "multiply their pixels by 16" in said

@@ -40,6 +40,8 @@ _FEWEST_PX = 16
 _LEAST = 1e-3
 # Grey levels of a photograph of one colour, with noise and JPEG, differ by less; those of one in the dark are below.
 PLAIN_STD, _BLACK_LEVEL = 2.0, 16.0
+# Largest values of numbers of 10 to 12 bits in a file of 16, whose white is 65535.
+_LOW_BITS = range(1 << 9, 1 << 12)
 # Reduction of photographs: JPEG subsamples colours, so that single pixels have none of their own.
 _SMALLER = 4
 # So many photographs, spread over the survey, are enough.
@@ -62,13 +64,16 @@ class ImageDetail:
     detail: np.ndarray  # (4,): see `detail_of`
     white: float  # [-]: share of its pixels that are white or beside white; see `saturated_pixels`
     is_plain: bool = False  # Whether it is black, as under a lens cap, or has one colour all over
+    low_bits: int | None = None  # Bits that its numbers need, where they need far fewer than the file has
 
 
 def image_detail(path: Path) -> ImageDetail:
     """Detail and white of a photograph."""
-    grey = grey_levels(read_rgb(path))
+    grey = grey_levels(pixels := read_rgb(path))
     is_plain = bool(np.std(grey) < PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
-    return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain)
+    largest = int(pixels.max())
+    low_bits = largest.bit_length() if pixels.dtype == np.uint16 and largest in _LOW_BITS else None
+    return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain, low_bits)
 
 
 def bytes_per_pixel(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> np.ndarray:

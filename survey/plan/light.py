@@ -230,7 +230,12 @@ def sharpness_text(found: Found) -> str:
         return "unknown: the photographs are too small"
     blurred = {name: float(value) for name, value in zip(clear, sharp, strict=True) if value < LEAST_SHARP}
     parts, advice = [], []
-    if plain:
+    low_bits = {image.low_bits for image in images}
+    if plain and None not in low_bits:
+        bits = max(filter(None, low_bits))
+        parts.append(f"photographs of 16 bits hold numbers of {bits} bits, which show as black")
+        advice.append(f"multiply their pixels by {1 << (16 - bits)}, the same in all")
+    elif plain:
         verb = "is" if len(plain) == 1 else "are"
         named = listed(plain, _MOST_NAMED)
         parts.append(f"{len(plain)} {of} {verb} black or of one colour all over, and show nothing: {named}")

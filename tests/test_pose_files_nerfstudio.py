@@ -83,6 +83,21 @@ def test_a_field_of_view_gives_the_focal_length(tmp_path, block):
     assert pose.lens.focal == pytest.approx((520.0, 520.0))
 
 
+def test_an_angle_alone_takes_the_size_of_the_photograph(tmp_path, block):
+    """Blender's and instant-ngp's form, whose names may have no suffix."""
+    frame = transforms(block)["frames"][0] | {"file_path": "./train/r_0"}
+    (tmp_path / "transforms.json").write_text(
+        json.dumps({"camera_angle_x": 2.0 * np.arctan(0.5 * 64 / 52.0), "frames": [frame]})
+    )
+    with pytest.raises(PosesError, match="w and h are missing, and no photograph of that name"):
+        read_poses(tmp_path / "transforms.json")
+    (tmp_path / "train").mkdir()
+    Image.new("RGB", (64, 48)).save(tmp_path / "train/r_0.png")
+    (pose,) = read_poses(tmp_path / "transforms.json").poses
+    assert (pose.lens.width, pose.lens.height) == (64, 48)
+    assert pose.lens.focal == pytest.approx((52.0, 52.0))
+
+
 def test_masks_are_found_below_the_file_and_nowhere_else(tmp_path, block):
     (tmp_path / "masks").mkdir()
     Image.fromarray(np.full(SIZE[::-1], 255, dtype=np.uint8)).save(tmp_path / "masks" / "0000.png")

@@ -12,6 +12,8 @@ from refract.lens import Lens, LensError
 from survey.errors import PosesError
 from survey.files.foreign_text import finite_number, finite_numbers, read_foreign_json
 from survey.files.paths import begins_with
+from survey.photos.exif import SUFFIXES
+from survey.photos.pixels import open_image, stored_size
 from survey.photos.poses import Pose, PoseFile, PoseFrame, is_rotation, nearest_rotation
 from survey.pose_files.format import Format, brown_lens, lens_number, lens_size, require_understood
 
@@ -59,7 +61,8 @@ def read_nerfstudio(path: Path) -> PoseFile:
         try:
             # Of the frame, else of the root; a focal length of the frame leaves no other one of the root.
             own = {key for keys in _FOCALS for key in keys if any(key in frame for key in keys)}
-            lens = _lens({**{key: value for key, value in data.items() if key not in own}, **frame})
+            values = {**{key: value for key, value in data.items() if key not in own}, **frame}
+            lens = _lens(values if {"w", "h"} & values.keys() else values | _size_of_photograph(path, name))
         except LensError as error:
             raise PosesError(f"{where}: {error}") from error
         saved_from_cam = _matrix(frame.get("transform_matrix"), 4)
@@ -123,6 +126,19 @@ def _matrix(value, num_rows: int) -> np.ndarray | None:
     if num_rows == 4 and len(rows) == 3:
         rows.append([0.0, 0.0, 0.0, 1.0])
     return None if len(rows) != num_rows or None in rows else np.array(rows, dtype=np.float64)
+
+
+def _size_of_photograph(path: Path, name: str) -> dict[str, int]:
+    """Its width and height, as files of Blender and instant-ngp that have an angle alone leave them to the photograph.
+
+    LensError where it is not beside the file.
+    """
+    found = next((p for ending in ("", *SUFFIXES) if (p := path.parent / f"{name}{ending}").is_file()), None)
+    if found is None:
+        raise LensError("w and h are missing, and no photograph of that name is below the file; write them into it")
+    with open_image(found) as image:
+        width, height = stored_size(image)
+    return {"w": width, "h": height}
 
 
 def _lens(values: dict) -> Lens:

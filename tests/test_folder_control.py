@@ -300,7 +300,9 @@ def test_check_says_it_before_structure_from_motion_too(tmp_path):
 def test_what_lies_in_the_folder_or_the_settings_without_being_used_is_said(tmp_path):
     folder = unposed(tmp_path / "s", ("[water]", "rotation_std_deg = 1\n[water]"))
     written(folder, gcp_list__txt=odm())
-    rotation, control = find_survey(folder).findings.warnings
+    (folder / "images/100_Timestamp.MRK").write_text("1\n")
+    positions, rotation, control = find_survey(folder).findings.warnings
+    assert positions.startswith("GNSS positions not read, of 100_Timestamp.MRK: ")
     assert rotation.startswith("[cameras] rotation_std_deg = ")
     assert control == 'gcp_list.txt is not used; for its control points write gcps = "gcp_list.txt" in [control]'
 

@@ -17,6 +17,7 @@ from geo.crs import EGM96_HEIGHT, height_unit_m, parse_crs
 from geo.errors import GeoError
 from geo.transformation import use_grids
 from refract.lens import MODELS, Lens, coefficients_of
+from survey.display.quantities import listed
 from survey.errors import FILE_NAME, ConfigError, Findings, PosesError, SurveyError
 from survey.files.paths import ReadFiles, require_plain_entries
 from survey.files.remote import is_url
@@ -39,6 +40,8 @@ MIN_VIEWS = 2
 GRIDS_FOLDER = "geoid"
 # Of a focal length and a principal point that are given and those of the poses file, as a share.
 _SAME = 0.01
+# Positions of a flight by a drone of DJI, and by RTKLIB.
+_OF_GNSS = (".mrk", ".pos")
 NO_WATER = (
     "no water was given, rays were not bent; ground under water lies about a quarter of its depth too high; write "
     f"[water] level_m in {FILE_NAME}, or dry = true, above its first table, where no ground is under water"
@@ -157,9 +160,25 @@ def _warnings_of(found: Found, transforms: Sequence[PositionTransform]) -> Itera
         yield from water_place_warnings(found.crs, exif_places(headers), config.water, found.levels)
         yield from datum_warnings(transforms)
         yield from find_unread(found.folder)
+        yield from _unread_positions(found)
         yield from unused_keys(Circumstances(config, headers))
     if not config.control.gcp_files and (found.folder / GCP_LIST).is_file():
         yield f'{GCP_LIST} is not used; for its control points write gcps = "{GCP_LIST}" in [control]'
+
+
+def _unread_positions(found: Found) -> Iterator[str]:
+    """Files of a drone's or RTKLIB's GNSS positions, where those of the photographs have no accuracy."""
+    if found.config.cameras.position_std_m is not None or any(
+        header.std_m or header.table_place for header in found.headers.values()
+    ):
+        return
+    folders = {found.folder, *(path.parent for path in found.images.values())}
+    names = sorted(path.name for folder in folders for path in folder.iterdir() if path.suffix.lower() in _OF_GNSS)
+    if names:
+        yield (
+            f"GNSS positions not read, of {listed(names, 2)}: write those at the exposures into geo.txt, with their "
+            "accuracy (image x y z 0 0 0 std std_up)"
+        )
 
 
 def _poses_path(folder: Path, config: SurveyConfig, images: Collection[str]) -> tuple[Path | None, Findings]:

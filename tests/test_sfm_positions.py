@@ -151,7 +151,8 @@ def serpentine(rng) -> np.ndarray:
 @pytest.mark.parametrize("same", [[3, 9], [3, 4, 5], range(20)])
 def test_photographs_with_one_position_are_named(rng, same):
     positions = serpentine(rng)
-    positions[list(same)] = positions[same[0]]
+    # Heights differ: places rounded to whole seconds.
+    positions[list(same), :2] = positions[same[0], :2]
     doubts = position_warnings(headers(positions))
     if len(same) == 20:
         assert doubts == ["all 20 images have the same GPS position to the last digit: it tells nothing of them"]

@@ -294,9 +294,12 @@ def _few(names: np.ndarray, far: np.ndarray) -> list[str]:
 
 
 def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarray | None) -> list[str]:
-    """Warnings about photographs (N,) of one position (N, 3), not taken at once as bands, brackets, rigs and bursts."""
+    """Warnings about photographs (N,) of one position (N, 3), not taken at once as bands, brackets, rigs and bursts.
+
+    Heights may differ: rounding to whole seconds leaves one latitude and longitude.
+    """
     alike = defaultdict(list)
-    for number, place in enumerate(places):
+    for number, place in enumerate(places[:, :2]):
         alike[place.tobytes()].append(number)
     if len(alike) == 1:
         return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]

@@ -307,6 +307,23 @@ def test_planes_have_no_bends_however_steep():
     assert np.abs(differences.matrix @ (rows == 4).astype(np.float32)).max() == 2.0
 
 
+def test_diagonals_of_the_normal_matrix_are_those_of_the_second_differences():
+    inside = np.ones((5, 7), dtype=bool)
+    inside[1, 2:4] = inside[4, 0] = False
+    differences = second_differences_of(SolverTile(0, 0, inside, np.ones(inside.sum(), dtype=bool)))
+    random, matrix = np.random.default_rng(5), differences.matrix.toarray()
+    stiffness = random.uniform(1.0, 2.0, len(matrix)).astype(np.float32)
+    information = random.uniform(1.0, 2.0, inside.size).astype(np.float32)
+    expected = np.diag(information)
+    expected[np.ix_(inside.ravel(), inside.ravel())] += matrix.T @ (stiffness[:, None] * matrix)
+    found = differences.normal_matrix(information, stiffness).toarray()
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    height = random.standard_normal(len(matrix.T)).astype(np.float32)
+    known = information[inside.ravel()]
+    right = known * height + differences.gradient(stiffness, height)
+    np.testing.assert_allclose(differences.solve(known - 1e-2, stiffness, right, 1e-6), height, atol=1e-4)
+
+
 def test_a_step_pulls_less_than_a_bend_of_the_roughness():
     differences = np.array([0.01, 1.0], dtype=np.float32)
     gradient = stiffness_of(differences, 0.01) * differences

@@ -67,10 +67,8 @@ def heights_from_half(solved: gauss_newton.TileSolution, half: Half, roughness: 
         stiffness = gauss_newton.stiffness_of(solved.differences.matrix @ height, roughness)
         right = half.information * (solved.height - height) - half.gradient
         right -= solved.differences.gradient(stiffness, height)
-        diagonal = half.information + solved.differences.squared @ stiffness + gauss_newton.LEAST_INFORMATION
-        matrix = gauss_newton.normal_matrix(half.information, solved.differences, stiffness)
         residual = gauss_newton.CG_RESIDUAL if number + 1 == _ROUNDS else gauss_newton.CG_RESIDUAL_BEFORE
-        height = height + gauss_newton.conjugate_gradients(matrix, right, diagonal, residual)
+        height = height + solved.differences.solve(half.information, stiffness, right, residual)
     return height
 
 

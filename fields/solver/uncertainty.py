@@ -12,7 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from fields.solver.gauss_newton import CG_RESIDUAL, LEAST_INFORMATION, TileSolution, conjugate_gradients, normal_matrix
+from fields.solver.gauss_newton import CG_RESIDUAL, LEAST_INFORMATION, TileSolution
 from fields.solver.tile import SolverTile
 
 # Information and stiffness are taken as constant over about the range in which heights are correlated [px].
@@ -83,9 +83,7 @@ def effective_information(tile: SolverTile, solved: TileSolution, response: floa
 def solve_normal_equations(solved: TileSolution, right: np.ndarray, response: float, residual: float) -> np.ndarray:
     """Heights (N,) for a right side (N,) of the normal equations with the effective information."""
     effective = np.float32(response) * solved.information
-    matrix = normal_matrix(effective, solved.differences, solved.stiffness)
-    diagonal = effective + solved.differences.squared @ solved.stiffness + LEAST_INFORMATION
-    return conjugate_gradients(matrix, right.astype(np.float32), diagonal, residual)
+    return solved.differences.solve(effective, solved.stiffness, right.astype(np.float32), residual)
 
 
 def residual_step(solved: TileSolution, response: float) -> tuple[np.ndarray, np.ndarray]:

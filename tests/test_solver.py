@@ -22,7 +22,7 @@ from fields.solver.roughness import roughness_of
 from fields.solver.tile import SolverTile, appearance_of, brightness_of, log_likelihood_ratio, tiles_of
 from fields.solver.uncertainty import expected_variances
 from fields.solver.views import Views
-from fields.solver.visibility import Occluder, Projector, lookup, lookup_window, project_tiles
+from fields.solver.visibility import DisplacementImage, Occluder, Projector, lookup, lookup_window, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves
@@ -449,6 +449,22 @@ def test_tiles_seen_together_are_seen_as_each_alone(device):
         assert alone.views == projected.views
         for name in ("position", "rise", "motion", "seen"):
             np.testing.assert_array_equal(getattr(alone, name), getattr(projected, name))
+
+
+def test_displacements_over_an_image_are_those_of_the_surface(device, rng):
+    projector = Projector(device, {0: camera(0.3, 0.4)}, WATER)
+    still, count = Waves.still(*projector.optics), 24
+    # Waves of five spacings and more, of slopes up to 0.1, over more than the photograph shows.
+    waves = ndimage.gaussian_filter(rng.standard_normal((1, count, count)), (0.0, 1.5, 1.5), mode="wrap")
+    waves = (0.1 * 8.0 * GSD * waves / waves.std()).astype(np.float32)
+    corner = np.full((1, 2), -0.5 * count * 8.0 * GSD)
+    surface = replace(still, corner=corner, spacing=8.0 * GSD, coefficients=waves, deep=DEPTH)
+    pixels = rng.uniform(0.0, SIZE, (5000, 2))
+    for heights in (rng.uniform(-1.1 * DEPTH, -0.3, 5000).astype(np.float32), np.ones(5000, dtype=np.float32)):
+        points = np.stack([np.asarray(each) for each in projector.points(0, pixels, heights)])
+        expected = surface.displacement(0, points)
+        found = DisplacementImage.of(0, projector, surface).at(pixels.T.astype(np.float32), heights)
+        assert np.sqrt(np.mean((found - expected) ** 2)) <= 0.03 * np.sqrt(np.mean(expected**2))
 
 
 @pytest.mark.parametrize("water", [TILTED, None], ids=["wet", "dry"])

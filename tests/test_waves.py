@@ -156,7 +156,7 @@ def test_rasters_have_the_displacements_of_the_solved_surfaces(drawn):
     for centre in centres:
         centre[:] = *random.uniform(-4.0, 14.0, 2), 40.0
     waves = Waves.still(centres, np.zeros(len(centres)), INDEX).with_surfaces(
-        drawn.found, np.zeros((2, 2, 2), dtype=np.float32), np.zeros(2)
+        drawn.found, np.zeros((2, 2, 2), dtype=np.float32), np.zeros(2), 3.0
     )
     first = drawn.displacements.view == 0
     side = SPACING * (np.arange(40) + 0.5)
@@ -188,10 +188,10 @@ def test_surfaces_are_read_as_they_were_written(drawn, tmp_path):
     assert load_rough_water(tmp_path) == (None, 0.0)
     num, random = drawn.found.grid.num_views, np.random.default_rng(3)
     still = Waves.still(np.array([[*random.uniform(-4.0, 14.0, 2), 40.0] for _ in range(num)]), np.zeros(num), INDEX)
-    waves = still.with_surfaces(drawn.found, np.zeros((2, 2, 2), dtype=np.float32), np.zeros(2))
+    waves = still.with_surfaces(drawn.found, np.zeros((2, 2, 2), dtype=np.float32), np.zeros(2), 3.0)
     save_rough_water(tmp_path, waves, 0.7)
     found, moved_px = load_rough_water(tmp_path)
-    assert moved_px == 0.7
+    assert (moved_px, found.deep) == (0.7, 3.0)
     points = np.array([[2.0, 5.0], [3.0, 4.0], [-3.0, -2.0]], dtype=np.float32)
     assert np.array_equal(found.displacement(1, points), waves.displacement(1, points))
     assert waves.displacement(1, points).any()

@@ -22,6 +22,7 @@ _INLIER = 0.2
 _LARGEST_PX = 2.5
 # Least of what a step usually leaves, in variances of the noise: that of photographs without noise is rounding.
 _LEAST_LEFT = 1e-6
+_DEEP = 0.95  # Quantile of depths
 # How wrong heights are is taken as alike within a Gauss window of this standard deviation, in cells.
 _ALIKE_CELLS = 4.0
 
@@ -159,8 +160,9 @@ def waves_of(
     size = np.bincount(view, weights=(posterior.shifts[0] ** 2).sum(axis=1))
     shown = int(size.argmax())
     shifts = np.concatenate([point[:, :2], *posterior.shifts], axis=1)[view == shown]
+    deep = float(np.quantile(still.tides[view] - point[:, 2], _DEEP))
     variances = _variances(point[first, :2], posterior.errors, spacing)
-    return replace(still.with_surfaces(posterior, *variances), shown=shown, shifts=shifts)
+    return replace(still.with_surfaces(posterior, *variances, deep), shown=shown, shifts=shifts)
 
 
 def _variances(place: np.ndarray, errors: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

@@ -96,8 +96,8 @@ class SecondDifferences:
                     diagonal[place:] += np.float32(factor * factors[number]) * at_first[: size - place]
         # Those below mirror those above it; a column has its place in all of them.
         below = {-step: np.append(each[step:], np.zeros(step, np.float32)) for step, each in diagonals.items() if step}
-        offsets, values = zip(*(diagonals | below).items(), strict=True)
-        return sparse.dia_array((np.stack(values), offsets), shape=(size, size))
+        every = diagonals | below
+        return sparse.dia_array((np.stack(list(every.values())), list(every)), shape=(size, size))
 
 
 def second_differences_of(tile: SolverTile) -> SecondDifferences:

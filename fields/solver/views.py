@@ -16,7 +16,7 @@ from fields.device import Device
 from fields.image_store import GreyImages, num_cached
 from fields.solver.gauss_newton import Start, TileSolution, solve
 from fields.solver.tile import MOST_PX, SolverTile, tiles_of
-from fields.solver.visibility import Occluder, Projector, TileProjection, project_tiles
+from fields.solver.visibility import DisplacementImage, Occluder, Projector, TileProjection, project_tiles
 from fields.sweep.block import Block
 from fields.sweep.maps import HeightMap
 from fields.waves.waves import Waves
@@ -85,6 +85,19 @@ class Views:
         return lambda view: occluder(view) if view in number else None
 
     @cached_property
+    def _by_waves(self) -> Callable[[int], DisplacementImage] | None:
+        """`DisplacementImage` of a view, None over still water; the last few are kept."""
+        if self.waves is None:
+            return None
+        waves, projector = self.waves, self.projector
+
+        @lru_cache(MOST_VIEWS + 1)
+        def displacements(view: int) -> DisplacementImage:
+            return DisplacementImage.of(view, projector, waves)
+
+        return displacements
+
+    @cached_property
     def projector(self) -> Projector:
         return Projector(self.device, self.cameras, self.water)
 
@@ -116,7 +129,7 @@ class Views:
         for batch in _batches(jobs):
             view, tolerance, tiles = self.views[batch[0].index], batch[0].tolerance, [job.tile for job in batch]
             views, occluder = [view, *batch[0].others], self._occluder
-            together = project_tiles(tiles, views, occluder, self.projector, tolerance, self.waves)
+            together = project_tiles(tiles, views, occluder, self.projector, tolerance, self._by_waves)
             for job, projected in zip(batch, together, strict=True):
                 start = Start.of(job.tile, occluder(view).height)
                 waiting.append((job, pool.submit(one, job, projected, start)))

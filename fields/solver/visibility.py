@@ -58,6 +58,10 @@ class Ground:
         return _solve_2x2(self.per_pixel[:, 0], self.per_pixel[:, 1], displacement)
 
 
+# Nodes of the displacements by waves over an image [px], whose shortest are eight times as long, and those beyond it.
+_NODE_PX, _NODE_RIM = 4, 2
+
+
 @dataclass(frozen=True)
 class TileProjection:
     """Projection of a tile into K photographs, that of the tile first; N pixels, float32."""
@@ -116,13 +120,14 @@ def project_tiles(
     occluder: Callable[[int], Any],
     projector: Projector,
     tolerance: float,
-    waves: Waves | None = None,
+    by_waves: Callable[[int], DisplacementImage] | None = None,
 ) -> list[TileProjection]:
     """Projections of tiles of the first of ``views`` into its photograph and those of others that show a tenth or more.
 
     Small tiles are carried into the other photographs together: a kernel takes as long to start as for 10,000 pixels.
     A point is hidden where the height map of the other photograph, confirmed by a third, is higher by more than
-    ``tolerance`` [m]; ``occluder`` gives the `Occluder` of a view, or None.
+    ``tolerance`` [m]; ``occluder`` gives the `Occluder` of a view, or None, ``by_waves`` how far waves displace
+    what it shows.
     """
     view, *others = views
     pixels = np.concatenate([tile.pixels for tile in tiles])
@@ -137,8 +142,8 @@ def project_tiles(
     own = np.ascontiguousarray(pixels.T, dtype=np.float32)
     unmoved, everywhere = np.zeros_like(own), np.ones(total, dtype=bool)
     ground = Ground.of(np.stack([host(projector.device, each) for each in points]).reshape(3, 4, total))
-    if waves is not None:
-        own = own + ground.in_pixels(waves.displacement(view, ground.points))
+    if by_waves is not None:
+        own = own + ground.in_pixels(by_waves(view).at(own, start))
     found = [[(view, own[:, part], unmoved[:, part], unmoved[:, part], everywhere[part])] for part in parts]
     for other in others:
         all_at, all_inside = projector.seen(other, points)
@@ -155,10 +160,9 @@ def project_tiles(
         shift = _solve_2x2(right - at, down - at, change) * np.float32(_STEP_PX)
         if (of_other := occluder(other)) is not None:
             inside[index] = ~_is_occluded(of_other, at.take(index, axis=1), start[index] + np.float32(tolerance))
-        if waves is not None:
-            near = ground[index]
-            aside = np.zeros_like(at)
-            aside[:, index] = near.in_pixels(waves.displacement(other, near.points)) / np.float32(_STEP_PX)
+        if by_waves is not None:
+            aside, beside = np.zeros_like(at), by_waves(other).at(at.take(index, axis=1), start[index])
+            aside[:, index] = ground[index].in_pixels(beside) / np.float32(_STEP_PX)
             at = at + (right - at) * aside[0] + (down - at) * aside[1]
         inside &= np.isfinite(shift).all(axis=0)
         for number in np.flatnonzero(shows):
@@ -190,6 +194,38 @@ def _is_occluded(occluder: Occluder, at: np.ndarray, height: np.ndarray) -> np.n
     occluder_height = lookup(occluder.height[rows, columns], x, y, cv2.INTER_LINEAR)
     agreeing = lookup(occluder.agreeing_once[rows, columns].astype(np.float32), x, y, cv2.INTER_LINEAR)
     return (occluder_height > height) & (agreeing > 0.5)
+
+
+@dataclass(frozen=True)
+class DisplacementImage:
+    """Displacements by waves over the image of a photograph: exact at nodes and two depths, smooth between them."""
+
+    nodes: np.ndarray  # (rows, columns, 4) float32: displacement (2) [m] at `depth` and its change (2) with the depth
+    depth: np.float32  # [m]
+    level: np.float32  # [m]: of the water over its plane
+
+    @staticmethod
+    def of(view: int, projector: Projector, waves: Waves) -> DisplacementImage:
+        """Of a photograph over the surface that was found for it."""
+        columns, rows = (-(-size // _NODE_PX) + 2 * _NODE_RIM for size in projector.size(view))
+        down, across = np.mgrid[:rows, :columns].reshape(2, -1)
+        pixels = (np.stack([across, down], axis=-1) - _NODE_RIM) * float(_NODE_PX)
+        level, depths = waves.tides[view], waves.deep * np.array([0.5, 1.0])
+        heights = np.repeat((level - depths).astype(np.float32), len(pixels))
+        found = projector.points(view, np.tile(pixels, (2, 1)), heights)
+        points = np.stack([host(projector.device, each) for each in found])
+        # Nodes beyond the image may have no ray that reaches the bed.
+        moved = np.nan_to_num(waves.displacement(view, points), posinf=0.0, neginf=0.0)
+        less, more = moved.reshape(2, 2, rows, columns).swapaxes(0, 1)
+        nodes = np.dstack([*less, *(more - less) / (depths[1] - depths[0])]).astype(np.float32)
+        return DisplacementImage(nodes, np.float32(depths[0]), np.float32(level))
+
+    def at(self, position: np.ndarray, height: np.ndarray) -> np.ndarray:
+        """Displacements (2, N) [m] of points that still water shows at positions (2, N) [px], at heights (N,) [m]."""
+        node = position / np.float32(_NODE_PX) + np.float32(_NODE_RIM)
+        moved, by_depth = interpolated(self.nodes, node, cv2.INTER_CUBIC).T.reshape(2, 2, -1)
+        depth = self.level - height
+        return np.where(depth > 0.0, moved + by_depth * (depth - self.depth), np.float32(0.0))
 
 
 class Projector:

@@ -83,6 +83,7 @@ class Waves:
     # (2, rows, columns) float32 [m^2]: variances of the height and the place of the bed by what is wrong with surfaces
     variance: np.ndarray
     variance_corner: np.ndarray  # (2,) [m]: of its first node; they are at the same spacing
+    deep: float = 1.0  # [m]: depth that 95 % of the bed does not reach
     sea: Sea | None = None
     common_std: float = 0.0  # [m]: of the error of all heights alike, by what is wrong with surfaces
     # still_std, left_std [m]: of heights by waves, were the water taken as still, and by what is wrong with surfaces
@@ -99,10 +100,10 @@ class Waves:
         none, origin = np.zeros((len(centres), 4, 4), dtype=np.float32), np.zeros(2)
         return Waves(centres, tides, n_water, np.zeros((len(centres), 2)), 1.0, none, none[:2], origin)
 
-    def with_surfaces(self, found: Posterior, variance: np.ndarray, variance_corner: np.ndarray) -> Waves:
+    def with_surfaces(self, found: Posterior, variance: np.ndarray, variance_corner: np.ndarray, deep: float) -> Waves:
         """The cameras over the surfaces that were found."""
         return replace(
-            self, corner=found.grid.corner, spacing=found.grid.spacing, coefficients=found.coefficients,
+            self, deep=deep, corner=found.grid.corner, spacing=found.grid.spacing, coefficients=found.coefficients,
             variance=variance, variance_corner=variance_corner, sea=found.sea, common_std=found.common_std,
             still_std=found.still_std, left_std=found.left_std, _rasters={},
         )  # fmt: skip

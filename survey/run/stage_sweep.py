@@ -45,7 +45,10 @@ SQUARES = "squares.json"
 FILES = (MAPS, KEPT, SQUARES, SATURATED, CONSISTENCY)
 # Where photographs were swept as over still water.
 ROUGH_WATER = "rough_water.npz"
-_OF_WAVES = ("centres", "tides", "n_water", "corner", "spacing", "coefficients", "variance", "variance_corner")
+_OF_WAVES = (
+    *("centres", "tides", "n_water", "corner", "spacing", "coefficients"),
+    *("variance", "variance_corner", "deep"),
+)
 # In the folder of the stage, while it lasts: maps that are worked on.
 SCRATCH = "scratch"
 # The absorption of the water, of a survey that does not state it.

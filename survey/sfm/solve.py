@@ -166,7 +166,8 @@ def _blocks(photographs: Photographs, work: Path, report: Callable[[str], None])
     if placed < (least := least_track(len(alias_of))):
         raise PosesError(
             f"structure from motion placed {placed} of {len(alias_of)} images, expected at least {least}: too "
-            f"few features match; fly with 70 % overlap over textured ground, or {GIVE_POSES}"
+            "few features match; look at Light and sharpness of bathynerf check, fly with 70 % overlap over textured "
+            f"ground, or {GIVE_POSES}"
         )
     name_of = {alias: name for name, alias in alias_of.items()}
     for image in (image for block in blocks for image in block.images.values()):

@@ -120,10 +120,10 @@ def processed(folder: Path, **changes) -> DrawnRun:
     return run
 
 
-def process_quietly(folder: Path) -> int:
+def process_quietly(folder: Path, **options) -> int:
     """Process a survey by the sweep alone, without a word; the exit code."""
     with Progress(verbosity=-1):
-        return process(folder, field="off")
+        return process(folder, field="off", **options)
 
 
 def inner90(distances: np.ndarray) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """A level that changes after a run: by little, the points are moved, by more the bed is searched again."""
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -9,7 +10,10 @@ import pytest
 from drawn_runs import drawn, process_quietly
 
 from survey.adjust.result.adjustment import read_adjustment
+from survey.compare.comparison import CompareOptions, compare_surfaces
+from survey.folder.survey import load_survey
 from survey.run.folder import RunDir
+from survey.run.products import TOLERANCES_M
 from survey.run.stages import MOST_RAISED_M
 from survey.run.stored import StoredBed, load_bed
 
@@ -26,9 +30,9 @@ def with_level(folder: Path, raised_m: float) -> Path:
     return folder
 
 
-def bed_and_searches(folder: Path) -> tuple[StoredBed, dict[str, str]]:
+def bed_and_searches(folder: Path, **options) -> tuple[StoredBed, dict[str, str]]:
     """The bed of the latest run of a survey, and the folders of its stages by name."""
-    process_quietly(folder)
+    process_quietly(folder, **options)
     run = RunDir(folder / "bathynerf")
     return load_bed(run.load_stage("bed")), run.result()["stages"]
 
@@ -66,37 +70,29 @@ def test_an_adjusted_survey_keeps_its_windows_and_is_not_searched_again(tmp_path
     assert run.cloud_path.read_bytes() == cloud
 
 
-def test_a_level_that_changes_by_little_moves_the_points_and_searches_nothing(first, tmp_path):
-    raised = -0.05
-    assert abs(raised) <= MOST_RAISED_M
+def test_by_little_the_points_are_moved_and_compared_anew_and_by_more_the_bed_is_searched_again(first, tmp_path):
     before, stages = bed_and_searches(first)
-    folder = with_level(shutil.copytree(first, tmp_path / "survey"), raised)
-    moved, kept = bed_and_searches(folder)
+    cloud = RunDir(first / "bathynerf").cloud_path.read_bytes()
+    folder = with_level(shutil.copytree(first, tmp_path / "survey"), MOST_RAISED_M)
+    truth = folder / "truth" / "reference.ply"
+    moved, kept = bed_and_searches(folder, reference=truth)
     assert {name for name in stages if stages[name] != kept[name]} == {"bed"}
+    run = RunDir(folder / "bathynerf")
+    options = CompareOptions(tolerances_m=TOLERANCES_M, bounds=load_survey(folder).bounds)
+    compared = json.loads(run.report_json_path.read_text(encoding="utf-8"))["comparison"]
+    distances = compare_surfaces(run.cloud_path, truth, options).figures.distances
+    assert compared["mean_m"] == pytest.approx(distances.mean_m)
 
-    shutil.rmtree(folder / "bathynerf")
-    searched, _ = bed_and_searches(folder)
+    beyond = 1.01
+    searched, other = bed_and_searches(with_level(folder, (beyond - 1.0) * MOST_RAISED_M))
+    assert not (set(stages.values()) | set(kept.values())) & set(other.values())
     middle = [float(np.median(found.points_crs[:, 2])) for found in (before, moved, searched)]
     # Straight down the bed sinks by (n - 1) of what the water rises.
-    assert middle[2] - middle[0] == pytest.approx(-0.333 * raised, rel=0.5)
-    assert abs(middle[1] - middle[2]) < SHARE * abs(middle[2] - middle[0])
+    assert middle[2] - middle[0] == pytest.approx(-0.333 * beyond * MOST_RAISED_M, rel=0.5)
+    assert abs(beyond * (middle[1] - middle[0]) - (middle[2] - middle[0])) < SHARE * abs(middle[2] - middle[0])
     np.testing.assert_allclose(np.median(moved.bed.depth), np.median(searched.bed.depth), atol=2e-3)
     assert (moved.bed.std >= before.bed.std).all()
     assert np.median(moved.bed.std) > np.median(before.bed.std)
 
-
-def test_a_level_that_changes_by_more_is_searched_again(first, tmp_path):
-    _, stages = bed_and_searches(first)
-    folder = with_level(shutil.copytree(first, tmp_path / "survey"), 1.01 * MOST_RAISED_M)
-    _, other = bed_and_searches(folder)
-    assert not set(stages.values()) & set(other.values())
-
-
-def test_the_level_before_gives_the_cloud_before(first, tmp_path):
-    folder = shutil.copytree(first, tmp_path / "survey")
-    cloud = folder / "bathynerf" / "cloud.las"
-    before = cloud.read_bytes()
-    process_quietly(with_level(folder, 0.02))
-    assert cloud.read_bytes() != before
-    process_quietly(with_level(folder, -0.02))
-    assert cloud.read_bytes() == before
+    process_quietly(with_level(folder, -beyond * MOST_RAISED_M))
+    assert run.cloud_path.read_bytes() == cloud

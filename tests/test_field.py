@@ -81,6 +81,7 @@ def test_a_field_is_trained_extracted_rendered_and_compared(folder, run):
     assert [step for step, *_ in training["history"]] == [1, 2, 3, 4]
     assert all(abs(db) < 60.0 for _, *both in training["history"] for db in both)
     assert min(report["cost"].values()) > 0.0
+    assert report["cost"]["rays_per_s"] == pytest.approx(4 * 32 / report["cost"]["wall_s"])
     with Image.open(folder / "f" / "training.png") as picture:
         assert min(picture.size) > 300
     # The bed slopes by a tenth over 8 m.
@@ -139,8 +140,14 @@ def test_the_same_training_again_computes_no_step(folder, run):
     after = torch.load(folder / "g" / "state.pt", weights_only=True)
     assert again["training"]["steps"] == after["step"] == 4
     torch.testing.assert_close(before["renderer"], after["renderer"], rtol=0.0, atol=0.0)
+    assert "rays_per_s" not in again["cost"]
     with pytest.raises(OutputError, match=r"a volume of other settings \(steps: 4 there, 3 asked for\); name another"):
         train_field(run, folder / "g", replace(SHORT, steps=3))
+    # A folder of an earlier version, which held out others.
+    path = folder / "g" / "settings.json"
+    path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "held_out"}))
+    with pytest.raises(OutputError, match=r"held_out: None there, photographs 0, 4, 8, \.\.\. asked for"):
+        train_field(run, folder / "g", SHORT)
 
 
 def test_moments_are_written_for_tensorboard_where_it_is_installed(folder, run):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pickle
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from itertools import count
 from pathlib import Path
@@ -229,13 +229,17 @@ def fit(
     return RestoredField(renderer, cells, recipe, water, recipe.steps), figures
 
 
-def reporting(stage: Step, rays: int) -> Callable[[float, list[float]], None]:
-    """Progress of a training of so many rays a step in a stage whose total is 1, with its error and pace in words."""
-    steps = count(1)
+def reporting(stage: Step, rays: int, steps: Iterator[int] | None = None) -> Callable[[float, list[float]], None]:
+    """Progress of a training of so many rays a step in a stage whose total is 1, with its error and pace in words.
+
+    ``steps``: numbers from 1 on, of which each step takes one.
+    """
+    steps = steps or count(1)
 
     def report(share: float, errors: list[float]) -> None:
         pace = next(steps) * rays / max(stage.seconds, 1e-9)
-        detail = f"{psnr_db(errors[-LAST_STEPS:]):.1f} dB, {pace:,.0f} rays/s"
+        last = errors[-LAST_STEPS:]
+        detail = f"squared error {sum(last) / len(last):.2g}, {psnr_db(last):.1f} dB, {pace:,.0f} rays/s"
         stage.advance(share - stage.done, detail=detail)
 
     return report

@@ -83,6 +83,9 @@ class VolumeOptions(FieldConfig):
         settings = {name: value for name, value in asdict(self).items() if name not in made}
         priors = None if self.monocular is None else priors_hash(Path(self.monocular))
         of_run = {"run": str(run.folder.path.absolute()), "result": run.stages}
+        if (every := self.held_every) is not None:
+            # Fields of before this key held out others of as many.
+            settings["held_out"] = f"photographs 0, {every}, {2 * every}, ..."
         return of_run | settings | {"monocular": priors}
 
     @property

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,8 @@ class Trained:
     figures: VolumeFigures
     scene: Scene
     options: VolumeOptions
-    cost: dict[str, float]  # Time of the steps, on the clock of this command's alone, and memory after them
+    # Time of the steps, on the clock of this command's alone, memory after them, and rays/s by that clock, if any
+    cost: dict[str, float]
 
     def held_views(self) -> Iterator[NovelView]:
         """Views of the cameras held out, each in an appearance that fits the left half of its photograph."""
@@ -80,7 +82,7 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
     )
     start = None if options.from_scratch else scene.cells_about_bed(training.cells, training.margin)
     with current().stage("Training", 1.0) as stage:
-        report, held = reporting(stage, training.rays), None if options.submodules else scene.held
+        report, held = reporting(stage, training.rays, steps := count(1)), None if options.submodules else scene.held
         try:
             proxy, figures = train_volume(
                 renderer, scene.train, training, report, cells=start, seed=options.seed, checkpoints=checkpoints,
@@ -93,6 +95,8 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
             ) from error
     memory = psutil.Process().memory_info().rss
     cost = {"wall_s": stage.seconds, "cpu_s": figures.cpu_s, "memory_bytes": memory}
+    if taken := next(steps) - 1:
+        cost["rays_per_s"] = taken * training.rays / stage.seconds
     field = RestoredField(renderer, proxy, options.recipe, flight.water, options.steps)
     return Trained(field, figures, scene, options, cost)
 

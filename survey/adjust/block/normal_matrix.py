@@ -21,6 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
@@ -190,7 +191,13 @@ class DenseFactor:
 
     def inverse(self) -> np.ndarray:
         """The inverse (P, P)."""
-        found = cho_solve(self.factor, np.eye(len(self.scale), order="F"), overwrite_b=True)
+        found, _ = dpotri(*self.factor)
+        # It has the upper triangle alone.
+        for start in range(0, len(found), _ROWS):
+            rows, after = slice(start, start + _ROWS), slice(start + _ROWS, None)
+            found[after, rows] = found[rows, after].T
+            upper = np.triu(found[rows, rows])
+            found[rows, rows] = upper + np.triu(upper, 1).T
         _scale_rows(found, self.scale)
         return found
 

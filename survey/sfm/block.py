@@ -75,13 +75,17 @@ def tracks_of(block: pycolmap.Reconstruction, names: Sequence[str]) -> TiePoints
     number = {image.image_id: at[image.name] for image in block.images.values() if image.has_pose}
     start: list[np.ndarray] = []
     rows: list[tuple[int, int, np.ndarray]] = []
-    for key in sorted(block.points3D):
-        point = block.points3D[key]
+    # Numbers of points differ from run to run: in the order of their tracks.
+    tracks = {
+        tuple(sorted((number[e.image_id], e.image_id, e.point2D_idx) for e in point.track.elements)): point.xyz
+        for point in block.points3D.values()
+    }
+    for track, place in sorted(tracks.items(), key=lambda item: item[0]):
         # A photograph may show a point twice, where two of its features were taken for one.
-        seen = {number[e.image_id]: block.images[e.image_id].points2D[e.point2D_idx].xy for e in point.track.elements}
+        seen = {view: block.images[image].points2D[feature].xy for view, image, feature in track}
         if len(seen) >= least:
-            rows += [(len(start), view, xy) for view, xy in sorted(seen.items())]
-            start.append(point.xyz)
+            rows += [(len(start), view, xy) for view, xy in seen.items()]
+            start.append(place)
     numbers = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2)
     pixel = np.array([row[2] for row in rows], dtype=np.float64).reshape(-1, 2)
     numbered, view = numbers.T

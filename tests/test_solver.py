@@ -307,9 +307,10 @@ def test_planes_have_no_bends_however_steep():
     assert np.abs(differences.matrix @ (rows == 4).astype(np.float32)).max() == 2.0
 
 
-def test_diagonals_of_the_normal_matrix_are_those_of_the_second_differences():
-    inside = np.ones((5, 7), dtype=bool)
-    inside[1, 2:4] = inside[4, 0] = False
+@pytest.mark.parametrize("shape", [(5, 7), (1, 7), (7, 1), (2, 2), (1, 1)])
+def test_diagonals_of_the_normal_matrix_are_those_of_the_second_differences(shape):
+    inside = np.ones(shape, dtype=bool)
+    inside[1:2, 2:4] = inside[4:5, 0] = False
     differences = second_differences_of(SolverTile(0, 0, inside, np.ones(inside.sum(), dtype=bool)))
     random, matrix = np.random.default_rng(5), differences.matrix.toarray()
     stiffness = random.uniform(1.0, 2.0, len(matrix)).astype(np.float32)
@@ -542,7 +543,7 @@ def test_slopes_by_noise_are_those_of_heights_that_are_noise_alone(rng):
     tile, solved = level(1e4, 0.01, size=80)
     std = float(np.sqrt(expected_variances(tile, solved, 1.0).noise.mean()))
     noisy = (3.0 * std * rng.standard_normal(len(tile))).astype(np.float32)
-    noisy[tile.number[30:33, 30:33].ravel()] = 5.0
+    noisy.reshape(tile.inside.shape)[30:33, 30:33] = 5.0
     moved = replace(solved, start=Start(solved.height - noisy, noisy))
     # Of the plane through nine independent heights each component is known to the root of a sixth of their variance.
     assert solver.sweep_slope_noise_ratio([(tile, moved)], 0.01, NOISE) == pytest.approx(3.0 / np.sqrt(6.0), rel=0.06)

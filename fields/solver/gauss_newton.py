@@ -48,9 +48,8 @@ class SecondDifferences:
     matrix: sparse.csr_matrix  # (M, N) sparse: of heights
     transposed: sparse.csr_matrix  # (N, M) sparse
     inside: np.ndarray  # (rows, columns) bool: the N pixels in the window of the tile
-    first: tuple[
-        np.ndarray, ...
-    ]  # Of those along rows, columns and across: the first pixel, by its number in the window
+    # Of those along rows, columns and across: the first pixel, by its number in the window
+    first: tuple[np.ndarray, ...]
 
     @cached_property
     def _touching(self) -> sparse.csr_matrix:
@@ -93,9 +92,9 @@ class SecondDifferences:
             for number, place in enumerate(places):
                 for other, factor in zip(places[: number + 1], factors, strict=False):
                     diagonal = diagonals.setdefault(place - other, np.zeros(size, dtype=np.float32))
-                    diagonal[place:] += np.float32(factor * factors[number]) * at_first[: size - place]
-        # Those below mirror those above it; a column has its place in all of them.
-        below = {-step: np.append(each[step:], np.zeros(step, np.float32)) for step, each in diagonals.items() if step}
+                    diagonal += np.float32(factor * factors[number]) * np.roll(at_first, place)
+        # Those below mirror those above it; a column has its place in all of them, and only zeros are rolled around.
+        below = {-step: np.roll(each, -step) for step, each in diagonals.items() if step}
         every = diagonals | below
         return sparse.dia_array((np.stack(list(every.values())), list(every)), shape=(size, size))
 
@@ -251,7 +250,7 @@ def shift_information(weight: np.ndarray, motion: np.ndarray) -> np.ndarray:
 
 
 def conjugate_gradients(
-    matrix: sparse.dia_array, right: np.ndarray, diagonal: np.ndarray, tolerance: float = CG_RESIDUAL
+    matrix: sparse.dia_array, right: np.ndarray, diagonal: np.ndarray, tolerance: float
 ) -> np.ndarray:
     """Solution x (N,) of A x = b by preconditioned conjugate gradients (Nocedal and Wright 2006, algorithm 5.3).
 

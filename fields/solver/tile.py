@@ -45,13 +45,6 @@ class SolverTile:
         rows, columns = self.places
         return np.stack([columns + (self.column + 0.5), rows + (self.row + 0.5)], axis=-1)
 
-    @cached_property
-    def number(self) -> np.ndarray:
-        """Number of each pixel of the window among the N; -1 where it is none of them."""
-        number = np.full(self.inside.shape, -1)
-        number[self.inside] = np.arange(len(self))
-        return number
-
     def of(self, image: np.ndarray) -> np.ndarray:
         """The N pixels of an image."""
         return self.window(image)[self.inside]

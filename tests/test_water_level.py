@@ -124,8 +124,10 @@ def test_a_damaged_gauge_is_named(tmp_path, rows, message):
 
 
 def test_a_reading_that_overlapping_downloads_repeat_counts_once(tmp_path):
-    write_gauge(tmp_path, "2024-06-01T10:00:00Z,1.0", "2024-06-01T11:00:00Z,1.1", "2024-06-01T13:00:00+02:00,1.10")
-    assert [reading.level_m for reading in read_series(tmp_path / "gauge.csv").readings] == [1.0, 1.1]
+    rows = "2024-06-01T10:00:00Z,1.0", "2024-06-01T11:00:00Z,1.1", "2024-06-01T13:00:00+02:00,1.10"
+    for some in (rows, rows[::-1]):
+        write_gauge(tmp_path, *some)
+        assert [reading.level_m for reading in read_series(tmp_path / "gauge.csv").readings] == [1.0, 1.1]
 
 
 def test_a_survey_with_a_level_is_left_as_it_is(tmp_path):

@@ -108,10 +108,10 @@ def read_series(path: Path, unit_m: float = 1.0, zero_m: float | None = None) ->
         level_m = number * (unit_m if unit is None else float(unit)) + (zero_m or 0.0)
         std_m = std_of(row.multiplied({"std": table.units.get("std", 1.0)}), "gauge")
         readings.append(Reading(where, moment, level_m, std_m, texts[name], is_marker))
-    if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
-        readings.reverse()
     # Downloads that overlap repeat readings.
     readings = [next(same) for _, same in groupby(readings, key=lambda reading: (reading.time, reading.level_m))]
+    if len(readings) > 1 and all(later.time < earlier.time for earlier, later in pairwise(readings)):
+        readings.reverse()
     if len(readings) < 2:
         raise ConfigError(f"{path} has {len(readings)} readings, expected two or more at times around the flight")
     for earlier, later in pairwise(readings):

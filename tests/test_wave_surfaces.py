@@ -2,7 +2,9 @@
 
 import json
 import math
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -164,3 +166,20 @@ def test_shifts_of_the_photograph_that_waves_displace_most_are_those_of_the_solv
         turned = SHIFTS[:, at : at + 2]
         np.testing.assert_allclose(np.sort(np.hypot(*found.T)), np.sort(np.hypot(*turned.T)), rtol=2e-3)
     assert len(surfaces.shifts_in_crs(50)[0]) < 100
+
+
+def test_the_picture_of_shifts_says_their_length_in_metres_whatever_the_crs_and_the_shape(block, tmp_path):
+    facts, surfaces = facts_of(block[1], block[0].bed), load_surfaces(solved(block, tmp_path / "run")[1], block[1])
+    # Five times as long as wide: the map is two thirds as wide as long.
+    narrow = replace(surfaces, shifts=surfaces.shifts * ([0.2] + [1.0] * 5))
+    feet = SimpleNamespace(crs_from_local=lambda points: narrow.frame.crs_from_local(points) / 0.3048)
+    in_metres, in_feet = (
+        draw_wave_shifts(tmp_path / "shifts.png", facts, replace(narrow, frame=frame)) for frame in (narrow.frame, feet)
+    )
+    assert in_metres.caption == in_feet.caption
+    place, before, _ = narrow.shifts_in_crs(800)
+    (wide, long), apart = np.ptp(place, axis=0), np.sqrt(np.prod(np.ptp(place, axis=0)) / len(place))
+    assert wide < long / 1.5
+    expected = 2.0 * np.sqrt(np.mean(before**2)) / apart * long / 1.5 / 8.0
+    found = float(re.search(r"means ([\d.]+)\s*mm", in_metres.caption)[1])
+    assert found == pytest.approx(1000.0 * expected, rel=0.1)

@@ -169,17 +169,19 @@ def draw_waves(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> canvas
 def draw_wave_shifts(path: Path, facts: ReportFacts, surfaces: WaveSurfaces) -> canvas.Picture:
     """How the photograph that waves displace most shows the bed displaced, before and after its surface was found."""
     place, before, after = surfaces.shifts_in_crs(_MOST_ARROWS)
-    rms, left = (float(np.sqrt(np.mean(each**2))) for each in (before, after))
+    # In metres, whatever the unit of the CRS.
+    rms, left = (float(np.sqrt(np.mean(surfaces.shifts[:, k : k + 2] ** 2))) for k in (2, 4))
     unit, (low, high) = LengthUnit.of([rms]), (limit(place, axis=0) for limit in (np.min, np.max))
     _, axes = canvas.map_canvas((float(low[0]), float(high[0]), float(low[1]), float(high[1])), facts.survey.frame.crs)
     # An arrow of two standard deviations spans the distance to the next.
-    scale = 2.0 * rms / np.sqrt(np.prod(high - low) / len(place))
+    apart = np.sqrt(np.prod(high - low) / len(place))
+    scale = 2.0 * np.sqrt(np.mean(before**2)) / apart
     for shift, colour, width in ((before, OBLIQUE, 0.002), (after, INK, 0.003)):
         axes.quiver(*place.T, *shift.T, color=colour, width=width, angles="xy", scale_units="xy", scale=scale)
     words = (
         "Displacements of cells of the bed against the other photographs, less what heights explain: light as over "
         "still water, dark with the surface that was found. An arrow an eighth as long as the map is wide means "
-        f"{unit.text(scale * (high - low)[0] / 8.0)}."
+        f"{unit.text(2.0 * rms / apart * np.ptp(axes.get_xlim()) / 8.0)}."
     )
     subtitle = (
         f"{figure_text(surfaces.shown)}, {unit.number(rms)} {unit.name} before and {unit.number(left)} {unit.name} "

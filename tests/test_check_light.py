@@ -205,10 +205,11 @@ def test_sixteen_bits_have_the_detail_of_eight(tmp_path, rng):
     np.testing.assert_allclose(sixteen.detail, eight.detail, rtol=0.02)
 
 
-def test_twelve_bits_in_files_of_sixteen_are_not_called_black(tmp_path):
+@pytest.mark.parametrize("times", [8, 16])
+def test_twelve_bits_in_files_of_sixteen_are_not_called_black(tmp_path, times):
     paths = {name: tmp_path / name for name in ("a.png", "b.png")}
     for seed, path in enumerate(paths.values()):
-        cv2.imwrite(str(path), textured(seed).astype(np.uint16) * 16)
+        cv2.imwrite(str(path), textured(seed).astype(np.uint16) * times)
     found = SimpleNamespace(images=paths, headers={name: SimpleNamespace(size_px=(400, 300)) for name in paths})
     said = sharpness_text(found)
     assert said.startswith("poor: photographs of 16 bits hold numbers of 12 bits")

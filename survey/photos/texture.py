@@ -72,7 +72,8 @@ def image_detail(path: Path) -> ImageDetail:
     grey = grey_levels(pixels := read_rgb(path))
     is_plain = bool(np.std(grey) < PLAIN_STD or np.quantile(grey, 0.99) < _BLACK_LEVEL)
     largest = int(pixels.max())
-    low_bits = largest.bit_length() if pixels.dtype == np.uint16 and largest in _LOW_BITS else None
+    # Sensors have 10 or 12: a factor for the 11 bits of the brightest that was looked at would overflow in others.
+    low_bits = (10 if largest < 1 << 10 else 12) if pixels.dtype == np.uint16 and largest in _LOW_BITS else None
     return ImageDetail(detail_of(grey), float(saturated_pixels(grey).mean()), is_plain, low_bits)
 
 

@@ -15,6 +15,7 @@ found by conjugate gradients; how wrong it is, by random draws of surfaces and n
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -212,20 +213,24 @@ def find_surfaces(d: Displacements, num_views: int, spacing: float, more_draws: 
     spectrum, noise = _start(d, grid, cells), 1.0
     waves = np.zeros((num_views, *spectrum.shape), dtype=np.complex64)
     drawn = []
-    for _ in range(ROUNDS):
-        root = np.sqrt(spectrum).astype(np.float32)
-        waves = np.divide(waves, root, out=np.zeros_like(waves), where=root > 0.0)
-        system = replace(system, root=root, noise=noise)
-        waves = system.solve(cells.weighted(measured), waves)
-        error = system.drawn_error(random)
-        found, wrong = (system.displacement(each) for each in (waves, error))
-        drawn.append(cells.free(cells.weighted(wrong)))
-        squares = (part * cells.left(cells.weighted(part)) for part in (measured - found, wrong))
-        noise = sum(float(each.sum(dtype=np.float64)) for each in squares) / cells.degrees_of_freedom
-        ratio = grid.smoothed((np.square(np.abs(waves)) + np.square(np.abs(error))).mean(axis=0))
-        spectrum, waves = spectrum * ratio**HASTE, waves * root
-    more = (system.displacement(system.drawn_error(random)) for _ in range(more_draws))
-    errors = np.array([*drawn[-DRAWS:], *(cells.free(cells.weighted(wrong)) for wrong in more)])
+    # The surfaces and a draw of their errors side by side; the numbers that are drawn are those of one thread.
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(ROUNDS):
+            root = np.sqrt(spectrum).astype(np.float32)
+            waves = np.divide(waves, root, out=np.zeros_like(waves), where=root > 0.0)
+            system = replace(system, root=root, noise=noise)
+            solution = pool.submit(system.solve, cells.weighted(measured), waves)
+            error = system.error_of(*system.drawn(random))
+            waves = solution.result()
+            found, wrong = (system.displacement(each) for each in (waves, error))
+            drawn.append(cells.free(cells.weighted(wrong)))
+            squares = (part * cells.left(cells.weighted(part)) for part in (measured - found, wrong))
+            noise = sum(float(each.sum(dtype=np.float64)) for each in squares) / cells.degrees_of_freedom
+            ratio = grid.smoothed((np.square(np.abs(waves)) + np.square(np.abs(error))).mean(axis=0))
+            spectrum, waves = spectrum * ratio**HASTE, waves * root
+        draws = [pool.submit(system.error_of, *system.drawn(random)) for _ in range(more_draws)]
+    more = (cells.free(cells.weighted(system.displacement(each.result()))) for each in draws)
+    errors = np.array([*drawn[-DRAWS:], *more])
     common = errors[:, :, 0].mean(axis=1)
     errors[:, :, 0] -= common[:, None]
     std = float(np.sqrt(np.mean(common**2)))
@@ -306,10 +311,14 @@ class System:
             direction = preconditioned + np.float32(square / before) * direction
         return waves
 
-    def drawn_error(self, random: np.random.Generator) -> np.ndarray:
-        """Error of the surfaces that are found of drawn ones, from their displacements with noise."""
+    def drawn(self, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Random surfaces, and their weighted displacements (M, 2) with noise."""
         shape = self.grid.num_views, *self.grid.shape
-        drawn = self.grid.transformed(random.standard_normal(shape, dtype=np.float32))
+        surfaces = self.grid.transformed(random.standard_normal(shape, dtype=np.float32))
         noise = np.einsum("mab,mb->ma", self.factor, random.standard_normal((len(self.factor), 2), dtype=np.float32))
-        weighted = self.cells.weighted(self.displacement(drawn)) + np.float32(np.sqrt(self.noise)) * noise
-        return self.solve(weighted, np.zeros_like(drawn)) - drawn
+        weighted = self.cells.weighted(self.displacement(surfaces)) + np.float32(np.sqrt(self.noise)) * noise
+        return surfaces, weighted
+
+    def error_of(self, surfaces: np.ndarray, weighted: np.ndarray) -> np.ndarray:
+        """Error of the surfaces that are found from weighted displacements (M, 2) of drawn ones."""
+        return self.solve(weighted, np.zeros_like(surfaces)) - surfaces

@@ -99,9 +99,12 @@ def test_the_uncertainty_of_a_check_point_itself_explains_its_difference(survey)
         found = checkpoints_of(changed(survey, checkpoints=(point,)), bed.xyz, GSD_M, bed.std)
         assert found.rows[0].difference_m == pytest.approx(-0.3, abs=ROUNDING_M)
         assert len(checkpoint_warnings(found)) == num
-        # One of a hundred is beyond by chance.
-        many = replace(found, rows=(*found.rows, *99 * [replace(found.rows[0], difference_m=0.0)]))
-        assert checkpoint_warnings(many) == []
+    # Of a hundred one lies beyond three standard deviations by chance, and none beyond four.
+    row = found.rows[0]
+    for sigmas, num in ((3.5, 0), (4.5, 1)):
+        one = replace(row, difference_m=sigmas * float(np.hypot(row.stated_m, row.std_m)))
+        many = replace(found, rows=(one, *99 * [replace(row, difference_m=0.0)]))
+        assert len(checkpoint_warnings(many)) == num
     *_, each = checkpoint_blocks(found)
     assert (each.rows[0][5], found.groups[0].own_m) == ("150", pytest.approx(0.15))
     both = checkpoints_of(changed(survey, checkpoints=(check(survey, "rod", at), known)), bed.xyz, GSD_M).groups[0]

@@ -155,7 +155,7 @@ def test_photographs_with_one_position_are_named(rng, same):
     positions[list(same), :2] = positions[same[0], :2]
     doubts = position_warnings(headers(positions))
     if len(same) == 20:
-        assert doubts == ["all 20 images have the same GPS position to the last digit: it tells nothing of them"]
+        assert doubts == ["all 20 images have the same latitude and longitude to the last digit: no positions"]
     else:
         (warning,) = [line for line in doubts if "to the last digit" in line]
         assert warning.endswith(": " + ", ".join(f"{i:04d}.jpg" for i in same[1:]))

@@ -60,6 +60,7 @@ class Ground:
 
 # Nodes of the displacements by waves over an image [px], whose shortest are eight times as long, and those beyond it.
 _NODE_PX, _NODE_RIM = 4, 2
+_STRIP = 1_000_000  # Numbers at nodes that are found at a time
 
 
 @dataclass(frozen=True)
@@ -208,16 +209,19 @@ class DisplacementImage:
     def of(view: int, projector: Projector, waves: Waves) -> DisplacementImage:
         """Of a photograph over the surface that was found for it."""
         columns, rows = (-(-size // _NODE_PX) + 2 * _NODE_RIM for size in projector.size(view))
-        down, across = np.mgrid[:rows, :columns].reshape(2, -1)
-        pixels = (np.stack([across, down], axis=-1) - _NODE_RIM) * float(_NODE_PX)
         level, depths = waves.tides[view], waves.deep * np.array([0.5, 1.0])
-        heights = np.repeat((level - depths).astype(np.float32), len(pixels))
-        found = projector.points(view, np.tile(pixels, (2, 1)), heights)
-        points = np.stack([host(projector.device, each) for each in found])
-        # Nodes beyond the image may have no ray that reaches the bed.
-        moved = np.nan_to_num(waves.displacement(view, points), posinf=0.0, neginf=0.0)
-        less, more = moved.reshape(2, 2, rows, columns).swapaxes(0, 1)
-        nodes = np.dstack([*less, *(more - less) / (depths[1] - depths[0])]).astype(np.float32)
+        nodes = np.empty((rows, columns, 4), dtype=np.float32)
+        # In strips: points take forty times the memory of their nodes.
+        for strip in np.array_split(np.arange(rows), -(-nodes.size // _STRIP)):
+            down, across = np.meshgrid(strip, np.arange(columns), indexing="ij")
+            pixels = (np.stack([across.ravel(), down.ravel()], axis=-1) - _NODE_RIM) * float(_NODE_PX)
+            heights = np.repeat((level - depths).astype(np.float32), len(pixels))
+            found = projector.points(view, np.tile(pixels, (2, 1)), heights)
+            points = np.stack([host(projector.device, each) for each in found])
+            # Nodes beyond the image may have no ray that reaches the bed.
+            moved = np.nan_to_num(waves.displacement(view, points), posinf=0.0, neginf=0.0)
+            less, more = moved.reshape(2, 2, *down.shape).swapaxes(0, 1)
+            nodes[strip] = np.dstack([*less, *(more - less) / (depths[1] - depths[0])])
         return DisplacementImage(nodes, np.float32(depths[0]), np.float32(level))
 
     def at(self, position: np.ndarray, height: np.ndarray) -> np.ndarray:

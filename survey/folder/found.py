@@ -173,7 +173,12 @@ def _unread_positions(found: Found) -> Iterator[str]:
     ):
         return
     folders = {found.folder, *(path.parent for path in found.images.values())}
-    names = sorted(path.name for folder in folders for path in folder.iterdir() if path.suffix.lower() in _OF_GNSS)
+    names = sorted(
+        path.name
+        for folder in folders
+        for path in folder.iterdir()
+        if path.suffix.lower() in _OF_GNSS and not path.name.startswith(".")
+    )
     if names:
         yield (
             f"GNSS positions not read, of {listed(names, 2)}: write those at the exposures into geo.txt, with their "

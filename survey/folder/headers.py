@@ -302,7 +302,7 @@ def _repeated_positions(names: np.ndarray, places: np.ndarray, seconds: np.ndarr
     for number, place in enumerate(places[:, :2]):
         alike[place.tobytes()].append(number)
     if len(alike) == 1:
-        return [f"all {len(names)} images have the same GPS position to the last digit: it tells nothing of them"]
+        return [f"all {len(names)} images have the same latitude and longitude to the last digit: no positions"]
     repeated = [
         number
         for first, *others in alike.values()

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -29,8 +30,8 @@ _NOTE = (
 # Radius around a check point within which points of the cloud are used, in ground sampling distances; points lie about
 # 1.2 of them apart.
 WITHIN_GSD = 5.0
-# Differences beyond this many stated standard deviations of the cloud cause a warning; a share as small as this of many
-# check points, as of photons, is beyond them by chance (0.3 % of normal errors).
+# Differences beyond this many stated standard deviations of the cloud cause a warning, and of many check points, as of
+# photons, those beyond what normal errors of all of them reach with this probability.
 _MOST_STD, _BY_CHANCE = 3.0, 0.01
 # Radius of the search for candidates, in that radius.
 _SEARCH = 4.0
@@ -204,15 +205,20 @@ def checkpoint_warnings(found: CheckpointAccuracy | None) -> list[str]:
     """A warning that names the check points whose difference the stated uncertainty does not explain."""
     if found is None:
         return []
-    far = [
-        f"{row.name} ({length(row.difference_m)}, stated {length(math.hypot(row.stated_m, row.std_m))})"
+    known = [
+        (row.name, row.difference_m, math.hypot(row.stated_m, row.std_m))
         for row in found.rows
         if row.difference_m is not None and row.stated_m is not None
-        and abs(row.difference_m) > _MOST_STD * math.hypot(row.stated_m, row.std_m)
-    ]  # fmt: skip
-    if len(far) <= _BY_CHANCE * sum(row.difference_m is not None for row in found.rows):
-        return []
-    return named(far, "check point", f"farther from the cloud than {_MOST_STD:g} standard deviations")
+    ]
+    # The more there are, the farther the farthest of them lies by chance.
+    beyond = NormalDist().inv_cdf(1.0 - 0.5 * _BY_CHANCE / max(len(known), 1))
+    most = round(max(_MOST_STD, beyond), 1)
+    far = [
+        f"{name} ({length(difference)}, stated {length(std)})"
+        for name, difference, std in known
+        if abs(difference) > most * std
+    ]
+    return named(far, "check point", f"farther from the cloud than {most:g} standard deviations")
 
 
 def _groups(rows: Sequence[CheckpointRow]) -> list[CheckpointGroup]:

@@ -93,10 +93,10 @@ def train(scene: Scene, flight: Flight, options: VolumeOptions, checkpoints: Che
                 f"the training in this folder cannot go on: its parameters are others, as of an earlier version "
                 f"({str(error)[:80]}); name another folder, and training begins anew"
             ) from error
-    memory = psutil.Process().memory_info().rss
-    cost = {"wall_s": stage.seconds, "cpu_s": figures.cpu_s, "memory_bytes": memory}
+    memory, wall_s = psutil.Process().memory_info().rss, stage.seconds
+    cost = {"wall_s": wall_s, "cpu_s": figures.cpu_s, "memory_bytes": memory}
     if taken := next(steps) - 1:
-        cost["rays_per_s"] = taken * training.rays / stage.seconds
+        cost["rays_per_s"] = taken * training.rays / wall_s
     field = RestoredField(renderer, proxy, options.recipe, flight.water, options.steps)
     return Trained(field, figures, scene, options, cost)
 
